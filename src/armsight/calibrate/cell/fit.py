@@ -112,14 +112,13 @@ class CellFit(CellData):
         k = WAVES / np.where(arm.revolute, 1.0, arm.length_m)[:, None]  # (n, w)
         g = np.zeros((len(wander.t_s), len(self.x), 2 * k.size))
         # spot by spot: within a stretch a joint may go through a whole wave
-        for block in range(len(g)):
-            spots = self.spots.take(np.flatnonzero(self.block == block))
-            turns = model.recording.log.at(model.times_s(self.x, spots))[0][:, :, None] * k
+        t_s, whitening = model.times_s(self.x, self.spots), self.spots.whitening(self.scale)
+        for block, (rows, _, J) in enumerate(model.stretches(self.x, self.spots, whitening, self.block)):
+            turns = model.recording.log.at(t_s[rows])[0][:, :, None] * k
             waves = np.concatenate([np.sin(turns), np.cos(turns)], axis=2)
             waves *= wander.std[:, None] / np.sqrt(len(WAVES))
-            J = spots.whitening(self.scale) @ model.columns(self.x, spots)[1]
             moved = J[:, :, wander.columns, None] * waves[:, None]
-            g[block] = J.reshape(-1, len(self.x)).T @ moved.reshape(2 * len(spots), -1)
+            g[block] = J.reshape(-1, len(self.x)).T @ moved.reshape(len(J) * 2, -1)
         return wander.left_of(self.normals, g)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -137,26 +137,32 @@ class CellModel:
 
     def normals(self, x: Array, spots: Spots, whitening: Array, block: NDArray[np.intp]) -> BlockNormals:
         """Return the normal equations of spots in blocks (m,), numbered from 0 and in order."""
-        count = int(block[-1]) + 1
-        P = len(x)
+        count, P = int(block[-1]) + 1, len(x)
         A, g, chi2 = np.zeros((count, P, P)), np.zeros((count, P)), np.zeros(count)
         residuals = np.empty((len(spots), 2))
+        for k, (rows, r, J) in enumerate(self.stretches(x, spots, whitening, block)):
+            flat, residuals[rows] = J.reshape(-1, P), r
+            A[k], g[k], chi2[k] = flat.T @ flat, flat.T @ r.ravel(), r.ravel() @ r.ravel()
         edges = np.searchsorted(block, np.arange(count + 1))
+        return BlockNormals(A=A, g=g, chi2=chi2, count=2.0 * np.diff(edges), residuals=residuals)
+
+    def stretches(
+        self, x: Array, spots: Spots, whitening: Array, block: NDArray[np.intp]
+    ) -> Iterator[tuple[slice, Array, Array]]:
+        """Yield of each block its rows, whitened residuals (m, 2) and their derivatives (m, 2, P); blocks in order."""
+        edges = np.searchsorted(block, np.arange(int(block[-1]) + 2))
         b = 0
-        while b < count:
+        while b < len(edges) - 1:
             # so many stretches at once as make the derivatives fit into a processor's cache
             end = max(int(np.searchsorted(edges, edges[b] + AT_ONCE, side="right")) - 1, b + 1)
-            rows = slice(edges[b], edges[end])
+            first, rows = edges[b], slice(edges[b], edges[end])
             part = spots.take(np.arange(edges[b], edges[end]))
             uv, J = self.columns(x, part)
-            residuals[rows] = np.einsum("mij,mj->mi", whitening[rows], uv - part.uv_px)
-            J = whitening[rows] @ J
+            r, J = np.einsum("mij,mj->mi", whitening[rows], uv - part.uv_px), whitening[rows] @ J
             for k in range(b, end):
-                flat = J[edges[k] - edges[b] : edges[k + 1] - edges[b]].reshape(-1, P)
-                r = residuals[edges[k] : edges[k + 1]].ravel()
-                A[k], g[k], chi2[k] = flat.T @ flat, flat.T @ r, r @ r
+                own = slice(edges[k] - first, edges[k + 1] - first)
+                yield slice(edges[k], edges[k + 1]), r[own], J[own]
             b = end
-        return BlockNormals(A=A, g=g, chi2=chi2, count=2.0 * np.diff(edges), residuals=residuals)
 
     def standing(self, x: Array, q: Array) -> tuple[Array, Array]:
         """Return pixels (k, V, n, 2) of all lights in all cameras where the arm stands at q (k, joints), and by x."""
