@@ -72,7 +72,7 @@ def series_of(poses: Sequence[TargetPose], *, timed: bool = True, apart: bool = 
     """
     n = len(poses)
     t_s, values, std = np.arange(float(n)), np.full((n, 6), np.nan), np.full((n, 6), np.nan)
-    R, C, status = np.empty((n, 3, 3)), np.empty((n, 3, 3)), []
+    R, C, status, ok = np.empty((n, 3, 3)), np.empty((n, 3, 3)), [], []
     for i, pose in enumerate(poses):
         status.append(pose.status)
         if timed:
@@ -81,19 +81,21 @@ def series_of(poses: Sequence[TargetPose], *, timed: bool = True, apart: bool = 
             values[i, :3] = pose.T_parent_target[:3, 3]
             std[i, :3] = np.sqrt(np.diag(pose.covariance)[:3])
             if pose.status.size == 6:
-                R[i], C[i] = pose.T_parent_target[:3, :3], pose.covariance[3:, 3:]
-    ok = np.flatnonzero([one.size == 6 for one in status])
-    if len(ok):
-        angles = euler_rad(Rotation.from_matrix(R[ok]))  # (m, 3)
+                R[len(ok)], C[len(ok)] = pose.T_parent_target[:3, :3], pose.covariance[3:, 3:]
+                ok.append(i)
+    if ok:
+        angles = euler_rad(Rotation.from_matrix(R[: len(ok)]))  # (m, 3)
         values[ok, 3:] = angles if apart else np.unwrap(angles, axis=0)
-        std[ok, 3:] = _euler_std(angles, C[ok])
+        std[ok, 3:] = _euler_std(angles, C[: len(ok)])
+    values /= SCALE
+    std /= SCALE
     return Series(
         t_s=t_s,
         timed=timed,
         apart=apart,
         status=tuple(status),
-        values=values / SCALE,
-        std=std / SCALE,
+        values=values,
+        std=std,
     )
 
 

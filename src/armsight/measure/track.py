@@ -17,6 +17,7 @@ from armsight.records import PoseStatus, TargetPose
 from armsight.records.by_value import ByValue
 from armsight.records.output import Row, TitledOutput, output
 
+NONE = np.empty(0)
 LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 UPPER = {n: np.triu_indices(n) for n in (3, 6)}
 
@@ -33,7 +34,7 @@ class PackedPoses(ByValue, Sequence[TargetPose]):
     def append(self, pose: TargetPose) -> None:
         """Keep one more."""
         T = pose.T_parent_target
-        blocks = ([] if T is None else T[:3].ravel(), _half(pose.covariance), _half(pose.systematic_covariance))
+        blocks = (NONE if T is None else T[:3].ravel(), _half(pose.covariance), _half(pose.systematic_covariance))
         self._numbers.append(pose.t_s)
         for block in (*blocks, pose.residual_px):
             self._numbers.extend(block)
@@ -87,7 +88,7 @@ class PackedPoses(ByValue, Sequence[TargetPose]):
 def _half(C: Array | None) -> Array:
     """Return the upper half of a matrix (n, n) by rows, or all of one that rounding has left unlike its transpose."""
     if C is None:
-        return np.empty(0)
+        return NONE
     return C[UPPER[len(C)]] if (C == C.T).all() else C.ravel()
 
 
