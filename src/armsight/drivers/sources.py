@@ -246,8 +246,7 @@ class VideoFile(FileSource):
                     stamp_s = float(np.nextafter(last_s, np.inf))
                 last_s = stamp_s
                 t_s = self._time_s(sequence, stamp_s if stamped else sequence / fps)
-                source = f"{self.name}:{sequence}"
-                yield Frame(image=image, t_s=t_s, sequence=sequence, source=source, unreadable=why)
+                yield Frame(image=image, t_s=t_s, sequence=sequence, source=f"{self.name}:{sequence}", unreadable=why)
                 sequence += 1
         self._check_end(sequence, end_s, self._said / rate)
 

@@ -72,7 +72,7 @@ def series_of(poses: Sequence[TargetPose], *, timed: bool = True, apart: bool = 
     """
     n = len(poses)
     t_s, values, std = np.arange(float(n)), np.full((n, 6), np.nan), np.full((n, 6), np.nan)
-    R, C, status, ok = np.empty((n, 3, 3)), np.empty((n, 3, 3)), [], []
+    R, C, status, ok = np.empty((n, 3, 3)), np.empty((n, 3, 3)), list[PoseStatus](), list[int]()
     for i, pose in enumerate(poses):
         status.append(pose.status)
         if timed:

@@ -24,6 +24,8 @@ RIVAL = 1.5
 BRIDGED = 3
 """Frames that a light may be missing for."""
 SHORTEST = 15
+PIECES, ROWS = 16, 120
+"""Pieces of ways used at first, those with the most motion, and spots of each."""
 STILL_PX = 3.0
 """Spots that stay within so much while the arm moves are lamps."""
 WINDOW, MOVING = 150, 1.0 / 3.0
@@ -73,6 +75,13 @@ def extent_px(uv_px: Array) -> float:
     """Return over how much a way (k, 2) extends, the wildest twentieth of its spots at each end left out."""
     low, high = np.percentile(uv_px, (5.0, 95.0), axis=0)
     return float((high - low).max())
+
+
+def best_pieces(spots: Spots, ways: Sequence[Index]) -> list[Index]:
+    """Return the pieces with the most motion, thinned."""
+    spread = [extent_px(spots.uv_px[rows]) * len(rows) for rows in ways]
+    best = sorted(range(len(ways)), key=lambda k: -spread[k])[:PIECES]
+    return [ways[k][np.linspace(0, len(ways[k]) - 1, min(ROWS, len(ways[k]))).astype(np.intp)] for k in best]
 
 
 def _joined(ways: list[_Way], uv: Array, now: int) -> dict[int, _Way]:

@@ -15,6 +15,7 @@ from armsight.calibrate.cell.assignment import (
     SHORTEST,
     NamedLights,
     assign,
+    best_pieces,
     moves,
     name_lights,
     places_on_flange,
@@ -41,7 +42,7 @@ from armsight.calibrate.cell.knowledge import (
 )
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
-from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start
+from armsight.calibrate.cell.start import Start, delays, find_start
 from armsight.calibrate.cell.wander import JointDrift
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
 from armsight.records import Progress, Target

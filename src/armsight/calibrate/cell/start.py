@@ -16,7 +16,7 @@ import scipy.linalg
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array, Index
-from armsight.calibrate.cell.assignment import extent_px
+from armsight.calibrate.cell.assignment import best_pieces
 from armsight.calibrate.cell.observations import JointLog, Spots
 from armsight.kinematics import Arm, fk
 
@@ -36,10 +36,8 @@ SETTLED = 1e-3
 FEW_ALTERNATIONS = 5
 STEPS_S = tuple(np.linspace(-0.12, 0.12, 7).tolist())
 """About each of them, in which the linear solution is looked for."""
-PIECES = 16
-"""Pieces of ways used at first, those with the most motion."""
-ROWS, QUICK_ROWS = 120, 40
-"""Spots used of each; while delays are tried, fewer."""
+QUICK_ROWS = 40
+"""Spots used of each piece while delays are tried."""
 QUICK_ALTERNATIONS = 40
 AS_ONE_M, AS_ONE_KEPT = 0.16, 2
 """Places along each axis of the flange at which all lights may be for a start; how many of them are gone on with."""
@@ -129,13 +127,6 @@ def _correlated(a: Array, b: Array) -> Array:
     """Return sum_i a[i + lag] b[i] for all lags from 1 - len(b) on."""
     n = len(a) + len(b) - 1
     return np.fft.irfft(np.fft.rfft(a, n) * np.fft.rfft(b[::-1], n), n)
-
-
-def best_pieces(spots: Spots, ways: Sequence[Index]) -> list[Index]:
-    """Return the pieces with the most motion, thinned."""
-    spread = [extent_px(spots.uv_px[rows]) * len(rows) for rows in ways]
-    best = sorted(range(len(ways)), key=lambda k: -spread[k])[:PIECES]
-    return [ways[k][np.linspace(0, len(ways[k]) - 1, min(ROWS, len(ways[k]))).astype(np.intp)] for k in best]
 
 
 def find_start(
