@@ -232,23 +232,22 @@ class VideoFile(FileSource):
         rate = capture.get(cv2.CAP_PROP_FPS)
         rate = rate if np.isfinite(rate) and rate > 0.0 else FPS
         fps = self._fps or rate
-        read: Iterator[tuple[float, NDArray[np.uint8]]]
-        read = ((stamp_s, self._convert(image)) for stamp_s, image in _stamped_images(capture, rate))
-        first = list(islice(read, FIRST))
-        stamps = [stamp_s for stamp_s, _ in first]
-        stamped = self._fps is None and self._times_s is None and stamps[-1:] > stamps[:1]
-        sequence, last_s, end_s, read = 0, -np.inf, 0.0, chain(first, read)
-        del first
-        for stamp_s, image in read:
-            why, end_s = "", max(end_s, stamp_s, 0.0 if stamps[-1:] > stamps[:1] else sequence / rate)
-            if stamped and stamp_s <= last_s:
-                why = f"its time stamp of {stamp_s:.6f} s is none: the frame before it has {last_s:.6f} s"
-                stamp_s = float(np.nextafter(last_s, np.inf))
-            last_s = stamp_s
-            t_s = self._time_s(sequence, stamp_s if stamped else sequence / fps)
-            source = f"{self.name}:{sequence}"
-            yield Frame(image=image, t_s=t_s, sequence=sequence, source=source, unreadable=why)
-            sequence += 1
+        # made grey in a thread of its own: the larger of two views' pictures would hold up both
+        with closing(Ahead(self._convert, _stamped_images(capture, rate), workers=1, ahead=1)) as read:
+            first = list(islice(read, FIRST))
+            stamps = [stamp_s for stamp_s, _ in first]
+            stamped = self._fps is None and self._times_s is None and stamps[-1:] > stamps[:1]
+            sequence, last_s, end_s, images = 0, -np.inf, 0.0, chain(first, read)
+            del first
+            for stamp_s, image in images:
+                why, end_s = "", max(end_s, stamp_s, 0.0 if stamps[-1:] > stamps[:1] else sequence / rate)
+                if stamped and stamp_s <= last_s:
+                    why = f"its time stamp of {stamp_s:.6f} s is none: the frame before it has {last_s:.6f} s"
+                    stamp_s = float(np.nextafter(last_s, np.inf))
+                last_s = stamp_s
+                t_s = self._time_s(sequence, stamp_s if stamped else sequence / fps)
+                yield Frame(image=image, t_s=t_s, sequence=sequence, source=f"{self.name}:{sequence}", unreadable=why)
+                sequence += 1
         self._check_end(sequence, end_s, self._said / rate)
 
     def _time_s(self, sequence: int, else_s: float) -> float:
@@ -258,12 +257,13 @@ class VideoFile(FileSource):
             raise wrong_times(self._times_s, self.name, sequence + 1)
         return float(self._times_s[sequence])
 
-    def _convert(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _convert(self, seen: tuple[float, NDArray[np.uint8]]) -> tuple[float, NDArray[np.uint8]]:
+        stamp_s, image = seen
         if image.ndim == 3 and not self._colour:
-            return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         if image.ndim == 2 and self._colour:
-            return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
-        return image
+            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+        return stamp_s, image
 
     def _check_end(self, count: int, last_s: float, length_s: float) -> None:
         if self._times_s is not None and count < len(self._times_s):

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from statistics import median, variance
+from statistics import median
 
 from armsight.drivers.moments import PAIR, Moment, Moments, ended_early
 from armsight.drivers.protocols import FrameSource
@@ -144,7 +144,7 @@ class TimedMoments(Moments):
         if abs(skew_s) > abs(self._largest_s):
             self._largest_s = skew_s
         if self.untimed and not self.apart and len(t_s) > 1:
-            self._spread_s2.append(2.0 * variance(t_s))
+            self._spread_s2.append(2.0 * sum((one_s - sum(t_s) / len(t_s)) ** 2 for one_s in t_s) / (len(t_s) - 1))
             if len(self._spread_s2) == INTERVALS:
                 self._tell_apart(math.sqrt(sum(self._spread_s2) / INTERVALS))
                 self._spread_s2.clear()

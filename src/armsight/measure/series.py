@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # loads its special functions where they are used
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.arrays import Array, Index, Mask
+from armsight.arrays import Array, Mask
 from armsight.geometry import euler_rad
 from armsight.records import PoseStatus, TargetPose
 from armsight.units import DEG, MM
@@ -71,36 +71,32 @@ def series_of(poses: Sequence[TargetPose], *, timed: bool = True, apart: bool = 
     timed: whether the poses' times are more than an assumption. apart: whether they are single shots.
     """
     n = len(poses)
-    values, std = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
+    t_s, values, std = np.arange(float(n)), np.full((n, 6), np.nan), np.full((n, 6), np.nan)
+    R, C, status, ok = np.empty((n, 3, 3)), np.empty((n, 3, 3)), list[PoseStatus](), list[int]()
     for i, pose in enumerate(poses):
+        status.append(pose.status)
+        if timed:
+            t_s[i] = pose.t_s
         if pose.T_parent_target is not None and pose.covariance is not None:
             values[i, :3] = pose.T_parent_target[:3, 3]
             std[i, :3] = np.sqrt(np.diag(pose.covariance)[:3])
-    ok = _ok(poses)
-    if len(ok):
-        angles = euler_rad(Rotation.from_matrix(_matrices(poses, ok)[:, :3, :3]))  # (m, 3)
+            if pose.status.size == 6:
+                R[len(ok)], C[len(ok)] = pose.T_parent_target[:3, :3], pose.covariance[3:, 3:]
+                ok.append(i)
+    if ok:
+        angles = euler_rad(Rotation.from_matrix(R[: len(ok)]))  # (m, 3)
         values[ok, 3:] = angles if apart else np.unwrap(angles, axis=0)
-        std[ok, 3:] = _euler_std(angles, _covariances(poses, ok)[:, 3:, 3:])
+        std[ok, 3:] = _euler_std(angles, C[: len(ok)])
+    values /= SCALE
+    std /= SCALE
     return Series(
-        t_s=np.array([pose.t_s for pose in poses]) if timed else np.arange(float(n)),
+        t_s=t_s,
         timed=timed,
         apart=apart,
-        status=tuple(pose.status for pose in poses),
-        values=values / SCALE,
-        std=std / SCALE,
+        status=tuple(status),
+        values=values,
+        std=std,
     )
-
-
-def _ok(poses: Sequence[TargetPose]) -> Index:
-    return np.array([i for i, pose in enumerate(poses) if pose.status.size == 6], dtype=np.intp)
-
-
-def _matrices(poses: Sequence[TargetPose], ok: Index) -> Array:
-    return np.array([poses[i].T_parent_target for i in ok], dtype=float).reshape(-1, 4, 4)
-
-
-def _covariances(poses: Sequence[TargetPose], ok: Index) -> Array:
-    return np.array([poses[i].covariance for i in ok], dtype=float).reshape(-1, 6, 6)
 
 
 def _euler_std(angles: Array, covariance: Array) -> Array:
@@ -143,14 +139,14 @@ class Errors:
 
 def errors_of(poses: Sequence[TargetPose], truth: Sequence[RigidTransform]) -> Errors:
     """Return the errors of the poses of status ok against the true ones, in step."""
-    n, ok = len(poses), _ok(poses)
+    n, ok = len(poses), np.array([i for i, pose in enumerate(poses) if pose.status.size == 6], dtype=np.intp)
     values, std, distance2 = np.full((n, 6), np.nan), np.full((n, 6), np.nan), np.full(n, np.nan)
     if len(ok):
         true = np.array([truth[i].as_matrix() for i in ok])  # (m, 4, 4)
-        seen = _matrices(poses, ok)
+        seen = np.array([poses[i].T_parent_target for i in ok], dtype=float)
         turn = seen[:, :3, :3] @ np.swapaxes(true[:, :3, :3], 1, 2)
         error = np.hstack([seen[:, :3, 3] - true[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()])  # (m, 6)
-        covariance = _covariances(poses, ok)
+        covariance = np.array([poses[i].covariance for i in ok], dtype=float)
         values[ok], std[ok] = error / SCALE, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) / SCALE
         full = np.linalg.matrix_rank(covariance, hermitian=True) == 6  # an exact pose claims nothing to be checked
         whitened = np.linalg.solve(covariance[full], error[full][:, :, None])[:, :, 0]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +14,98 @@ from armsight.arrays import Array
 from armsight.columns import POSE6
 from armsight.geometry import euler_rad
 from armsight.records import PoseStatus, TargetPose
+from armsight.records.by_value import ByValue
 from armsight.records.output import Row, TitledOutput, output
+
+NONE = np.empty(0)
+LAST_ROW = (0.0, 0.0, 0.0, 1.0)
+UPPER = {n: np.triu_indices(n) for n in (3, 6)}
+
+
+class PackedPoses(ByValue, Sequence[TargetPose]):
+    """Poses in the order of time, kept as their numbers: a third of what the records take. Each is made where asked."""
+
+    def __init__(self, poses: Iterable[TargetPose] = ()) -> None:
+        self._numbers, self._ends = array("d"), array("q", (0,))
+        self._words: list[tuple[Any, ...]] = []
+        for pose in poses:
+            self.append(pose)
+
+    def append(self, pose: TargetPose) -> None:
+        """Keep one more."""
+        T = pose.T_parent_target
+        blocks = (NONE if T is None else T[:3].ravel(), _half(pose.covariance), _half(pose.systematic_covariance))
+        self._numbers.append(pose.t_s)
+        for block in (*blocks, pose.residual_px):
+            self._numbers.extend(block)
+        self._ends.append(len(self._numbers))
+        words = (pose.status, pose.why, pose.parent, pose.spots, pose.origin_known, *map(len, blocks))
+        self._words.append(self._words[-1] if self._words[-1:] == [words] else words)
+
+    def restate(self, status: PoseStatus, stated: Callable[[TargetPose], TargetPose]) -> int:
+        """Give each of a status that of what a function makes of it, and the reason; return how many it made anew."""
+        changed = 0
+        for k, words in enumerate(self._words):
+            if words[0] is not status:
+                continue
+            before = self[k]
+            after = stated(before)
+            if after is not before:
+                self._words[k] = (after.status, after.why, *words[2:])
+                changed += 1
+        return changed
+
+    def __len__(self) -> int:
+        return len(self._words)
+
+    @overload
+    def __getitem__(self, at: int) -> TargetPose: ...
+    @overload
+    def __getitem__(self, at: slice) -> tuple[TargetPose, ...]: ...
+    def __getitem__(self, at: int | slice) -> TargetPose | tuple[TargetPose, ...]:
+        if isinstance(at, slice):
+            return tuple(self[k] for k in range(*at.indices(len(self))))
+        at = range(len(self))[at]
+        numbers = np.frombuffer(self._numbers[self._ends[at] : self._ends[at + 1]])
+        status, why, parent, spots, origin_known, n_pose, n_covariance, n_systematic = self._words[at]
+        after_pose = 1 + n_pose
+        after_covariance = after_pose + n_covariance
+        after_systematic = after_covariance + n_systematic
+        return TargetPose(
+            t_s=float(numbers[0]),
+            status=status,
+            parent=parent,
+            spots=spots,
+            T_parent_target=np.append(numbers[1:after_pose], LAST_ROW).reshape(4, 4) if n_pose else None,
+            covariance=_square(numbers[after_pose:after_covariance]),
+            residual_px=numbers[after_systematic:],
+            why=why,
+            systematic_covariance=_square(numbers[after_covariance:after_systematic]),
+            origin_known=origin_known,
+        )
+
+
+def _half(C: Array | None) -> Array:
+    """Return the upper half of a matrix (n, n) by rows, or all of one that rounding has left unlike its transpose."""
+    if C is None:
+        return NONE
+    return C[UPPER[len(C)]] if (C == C.T).all() else C.ravel()
+
+
+def _square(half: Array) -> Array | None:
+    n = {0: 0, 6: 3, 9: 3, 21: 6, 36: 6}[len(half)]
+    if len(half) == n * n:
+        return half.reshape(n, n) if n else None
+    C = np.empty((n, n))
+    C[UPPER[n]] = C.T[UPPER[n]] = half
+    return C
 
 
 @output
 class PoseTrack(TitledOutput):
     """Poses of the target in the order of time; its file is poses.csv, or TUM with the complete ones (.tum, .txt)."""
 
-    poses: tuple[TargetPose, ...] = ()
+    poses: Sequence[TargetPose] = ()
 
     def __len__(self) -> int:
         return len(self.poses)

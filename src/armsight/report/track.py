@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy  # loads its ndimage where it is used
 
 from armsight.arrays import Array
 from armsight.measure.series import Series
@@ -241,8 +240,8 @@ def scatter_of(series: Series) -> tuple[Array, bool] | None:
     half = NEIGHBOURS // 2
     for start, stop in runs(np.asarray(np.isfinite(full).all(axis=1))):
         if stop - start >= NEIGHBOURS:
-            inside = scipy.ndimage.correlate1d(full[start:stop], PARABOLA, axis=0)
-            smooth[start + half : stop - half] = inside[half:-half]
+            inside = (weight * full[start + k : stop - 2 * half + k] for k, weight in enumerate(PARABOLA))
+            smooth[start + half : stop - half] = sum(inside)
     known = np.isfinite(smooth[:, 0])
     if not known.any():
         return None

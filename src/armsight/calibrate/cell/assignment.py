@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-import scipy  # loads its spatial search where it is used
 
 from armsight.arrays import Array, Index
 from armsight.calibrate.cell.model import CellModel
@@ -25,6 +24,8 @@ RIVAL = 1.5
 BRIDGED = 3
 """Frames that a light may be missing for."""
 SHORTEST = 15
+PIECES, ROWS = 16, 120
+"""Pieces of ways used at first, those with the most motion, and spots of each."""
 STILL_PX = 3.0
 """Spots that stay within so much while the arm moves are lamps."""
 WINDOW, MOVING = 150, 1.0 / 3.0
@@ -76,20 +77,26 @@ def extent_px(uv_px: Array) -> float:
     return float((high - low).max())
 
 
+def best_pieces(spots: Spots, ways: Sequence[Index]) -> list[Index]:
+    """Return the pieces with the most motion, thinned."""
+    spread = [extent_px(spots.uv_px[rows]) * len(rows) for rows in ways]
+    best = sorted(range(len(ways)), key=lambda k: -spread[k])[:PIECES]
+    return [ways[k][np.linspace(0, len(ways[k]) - 1, min(ROWS, len(ways[k]))).astype(np.intp)] for k in best]
+
+
 def _joined(ways: list[_Way], uv: Array, now: int) -> dict[int, _Way]:
     """Return which way each spot (k,) goes on with: each the other's nearest, and no rival near."""
     ahead = np.array([way.uv + way.step * (now - way.frame) for way in ways])
-    back, there = scipy.spatial.cKDTree(ahead), scipy.spatial.cKDTree(uv)
-    near, which = back.query(uv, k=min(2, len(ways)), distance_upper_bound=GATE_PX * RIVAL)
-    near, which = np.reshape(near, (len(uv), -1)), np.reshape(which, (len(uv), -1))
-    mutual = np.atleast_1d(there.query(ahead)[1])
-    out = {}
-    for k in range(len(uv)):
-        # an ended way costs a piece, a mixed one the start
-        rival = near[k, 1] if near.shape[1] > 1 else np.inf
-        if near[k, 0] < GATE_PX and mutual[which[k, 0]] == k and rival > RIVAL * near[k, 0]:
-            out[k] = ways[which[k, 0]]
-    return out
+    far = np.hypot(uv[:, :1] - ahead[:, 0], uv[:, 1:] - ahead[:, 1])  # (k, ways)
+    which, mutual = far.argmin(axis=1).tolist(), far.argmin(axis=0).tolist()
+    near, *rivals = np.partition(far, min(1, len(ways) - 1), axis=1).T[:2].tolist()
+    # an ended way costs a piece, a mixed one the start
+    rivals = rivals or [[np.inf] * len(uv)]
+    return {
+        k: ways[way]
+        for k, (way, at, rival) in enumerate(zip(which, near, rivals[0], strict=True))
+        if at < GATE_PX and mutual[way] == k and rival > RIVAL * at
+    }
 
 
 NEAR = 0.35
@@ -193,10 +200,7 @@ def _misfit(at: Array, shape: Array) -> float:
 
 def assign(model: CellModel, x: Array, spots: Spots, gate_px: Sequence[float]) -> Spots:
     """Return the spots that are of a light, by where each would be seen; gate_px: of each camera."""
-    far = np.empty((len(spots), len(model.lights)))
-    for k in range(len(model.lights)):
-        seen = model.pixels(x, spots.of_lights(np.full(len(spots), k)))
-        far[:, k] = np.linalg.norm(seen - spots.uv_px, axis=1)
+    far = np.linalg.norm(model.pixels_of_all(x, spots) - spots.uv_px[:, None], axis=2)
     far[~np.isfinite(far)] = np.inf
     order = np.sort(far, axis=1)
     light = np.argmin(far, axis=1)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from armsight.arrays import Array
@@ -82,22 +83,17 @@ def suspicions(model: CellModel, found: CellFit) -> list[Suspicion]:
     out: list[Suspicion] = []
     edge = round(EDGE_S / BLOCK_S)
     for cause, part, U in _changes(model, found.x):
-        AU = system.normals.A @ U
-        best: Suspicion | None = None
         # near the ends a change has too little behind it to be told from the rest
-        for b in range(edge, len(edges) - edge):
-            each = system.tested(cause, part, U, AU, b, float(t[edges[b]]))
-            if best is None or each.gain > best.gain:
-                best = each
-        if best is not None:
-            out.append(best)
+        begins = np.arange(edge, len(edges) - edge)
+        if len(begins):
+            out.append(system.likeliest(cause, part, U, begins, t[edges]))
     # what gives way does so all along; all joints that carry something are one suspicion
     soft = model.arm.sags
     if soft and not set(soft) & set(found.free):
         U = np.zeros((len(found.x), len(soft)))
         for k, name in enumerate(soft):
             U[model.names.index(name), k] = 1.0
-        out.append(system.tested(Cause.ELASTIC, "", U, system.normals.A @ U, 0, None))
+        out.append(system.likeliest(Cause.ELASTIC, "", U, np.zeros(1, np.intp), None))
     return sorted(out, key=lambda each: -each.evidence)
 
 
@@ -163,47 +159,58 @@ class _System:
     free: NDArray[np.intp]
     H: Array
     wander: JointDrift | None
-    C: Array
     chol: Array
-    right: Array
+    followed: Array
+    """(b, n, P + 1): how far w goes with each parameter, and by the residuals."""
 
     @classmethod
     def of(cls, model: CellModel, found: CellFit) -> _System:
-        free = found.places
+        free, wander, normals = found.places, found.wander, found.normals
         H = found.information(model)[np.ix_(free, free)]
-        if found.wander is None:
-            none = np.zeros((0, 0))
-            return cls(normals=found.normals, free=free, H=H, wander=None, C=none, chol=none, right=np.zeros(0))
-        C, chol, right = found.wander.system(found.normals)
-        half = half_solved(chol, np.column_stack([C, right]))
-        return cls(
-            normals=found.normals, free=free, H=H, wander=found.wander, C=half[:, :-1], chol=chol, right=half[:, -1]
+        chol, followed = np.zeros((0, 0)), np.zeros((len(normals.A), 0, len(found.x) + 1))
+        if wander is not None:
+            C, chol, right = wander.system(normals)
+            both = np.column_stack([C, right])
+            followed = scipy.linalg.cho_solve_banded((chol, True), both, check_finite=False)
+            followed = followed.reshape(len(normals.A), -1, both.shape[1])
+        return cls(normals=normals, free=free, H=H, wander=wander, chol=chol, followed=followed)
+
+    def likeliest(self, cause: Cause, part: str, U: Array, begins: NDArray[np.intp], t_s: Array | None) -> Suspicion:
+        """Return what directions U (P, k) would take off that apply from the best of some stretches on.
+
+        t_s (b,): when the stretches begin, where a moment is told.
+        """
+        AU = self.normals.A @ U  # (b, P, k)
+        at = slice(0, 0) if self.wander is None else self.wander.columns
+        n = self.followed.shape[1]
+        rows = AU[:, at]
+        # the straying follows from its last stretch backwards: what it takes of a change sums up from the change on
+        since = _summed(AU - np.einsum("bnk,bnp->bpk", rows, self.followed[..., :-1]), begins)
+        pull = _summed(self.normals.g @ U - np.einsum("bnk,bn->bk", rows, self.followed[..., -1]), begins)
+        own = U.T @ _summed(AU, begins)
+        S = own.copy()
+        for k, b in enumerate(begins if n else ()):
+            # rows before the change are zero, and stay so through the triangular solve
+            half = half_solved(self.chol[:, b * n :], rows[b:].reshape(-1, U.shape[1]))
+            S[k] -= half.T @ half
+        N = since[:, self.free]
+        # all that was fitted may follow the change: only what is left of the directions counts
+        S -= N.swapaxes(1, 2) @ np.linalg.solve(self.H, N)
+        # in units of what each direction does by itself, or metres and radians would lose each other in rounding
+        size = np.sqrt(np.maximum(np.diagonal(own, axis1=1, axis2=2), 1e-300))
+        scaled = S / (size[:, :, None] * size[:, None]) + 1e-9 * np.eye(U.shape[1])
+        step = -np.linalg.solve(scaled, (pull / size)[:, :, None])[:, :, 0]
+        gain = -(step * pull / size).sum(axis=1)
+        k = int(np.argmax(gain))
+        value, begin = step[k] / size[k], int(begins[k])
+        count = max(float(self.normals.count[begin:].sum()), 1.0)
+        visible = float(np.sqrt(max(value @ own[k] @ value, 0.0) / count))
+        told_s = None if t_s is None else float(t_s[begin])
+        return Suspicion(
+            cause=cause, part=part, t_s=told_s, gain=float(gain[k]), k=U.shape[1], size=value, visible=visible
         )
 
-    def tested(self, cause: Cause, part: str, U: Array, AU: Array, begin: int, t_s: float | None) -> Suspicion:
-        """Return what directions U (P, k) would take off that apply from stretch begin on; AU (b, P, k): A @ U."""
-        AU, g = AU[begin:], self.normals.g[begin:]
-        everything = AU.sum(axis=0)
-        own = U.T @ everything
-        S, N, grad = own.copy(), everything.T, U.T @ g.sum(axis=0)
-        if self.wander is not None:
-            at = self.wander.columns
-            n = len(at)
-            rows = AU[:, at].reshape(-1, U.shape[1])
-            # rows before the change are zero, and stay so through the triangular solve
-            half = half_solved(self.chol[:, begin * n :], rows)
-            S -= half.T @ half
-            N = N - half.T @ self.C[begin * n :]
-            grad = grad - half.T @ self.right[begin * n :]
-        N = N[:, self.free]
-        # all that was fitted may follow the change: only what is left of the directions counts
-        S = S - N @ np.linalg.solve(self.H, N.T)
-        # in units of what each direction does by itself, or metres and radians would lose each other in rounding
-        size = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        scaled = S / np.outer(size, size) + 1e-9 * np.eye(len(S))
-        step = -np.linalg.solve(scaled, grad / size)
-        gain = float(-step @ (grad / size))
-        value = step / size
-        count = max(float(self.normals.count[begin:].sum()), 1.0)
-        visible = float(np.sqrt(max(value @ own @ value, 0.0) / count))
-        return Suspicion(cause=cause, part=part, t_s=t_s, gain=gain, k=U.shape[1], size=value, visible=visible)
+
+def _summed(each: Array, begins: NDArray[np.intp]) -> Array:
+    """Return the sums of stretches (b, ...) from each of some on to the end."""
+    return np.asarray(np.cumsum(each[::-1], axis=0)[::-1][begins])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ FEWEST_TOLD = 4.0
 """Corrections by which a class's deviation is told, at least: of fewer nobody could say."""
 LEAST = {"length_m": 5e-5, "zero_rad": 1e-4, "angle_rad": 1e-4}
 """No arm is built better."""
+NEAR_DAMPING = 1e-8
+"""Near a minimum each tenfold more costs a step: what cameras, base and arm have in common is seen by 1e-6 of each."""
 LEAST_LINK_M = 1e-3
 """A shorter length is an axis that should meet another, and does not."""
 
@@ -110,14 +112,13 @@ class CellFit(CellData):
         k = WAVES / np.where(arm.revolute, 1.0, arm.length_m)[:, None]  # (n, w)
         g = np.zeros((len(wander.t_s), len(self.x), 2 * k.size))
         # spot by spot: within a stretch a joint may go through a whole wave
-        for block in range(len(g)):
-            spots = self.spots.take(np.flatnonzero(self.block == block))
-            turns = model.recording.log.at(model.times_s(self.x, spots))[0][:, :, None] * k
+        t_s, whitening = model.times_s(self.x, self.spots), self.spots.whitening(self.scale)
+        for block, (rows, _, J) in enumerate(model.stretches(self.x, self.spots, whitening, self.block)):
+            turns = model.recording.log.at(t_s[rows])[0][:, :, None] * k
             waves = np.concatenate([np.sin(turns), np.cos(turns)], axis=2)
             waves *= wander.std[:, None] / np.sqrt(len(WAVES))
-            J = spots.whitening(self.scale) @ model.columns(self.x, spots)[1]
             moved = J[:, :, wander.columns, None] * waves[:, None]
-            g[block] = J.reshape(-1, len(self.x)).T @ moved.reshape(2 * len(spots), -1)
+            g[block] = J.reshape(-1, len(self.x)).T @ moved.reshape(len(J) * 2, -1)
         return wander.left_of(self.normals, g)
 
 
@@ -167,8 +168,12 @@ def fit_cell(
     data: CellData,
     free: Collection[str],
     known: Knowledge,
+    damping: float = NEAR_DAMPING,
 ) -> CellFit:
-    """Return the fit of the parameters named in free, from x (P,) on. Raises NotConverged, Undetermined."""
+    """Return the fit of the parameters named in free, from x (P,) on. Raises NotConverged, Undetermined.
+
+    damping: Marquardt's at first; the default is for an x that an earlier fit has left.
+    """
     bundle = _Bundle.of(model, data, known, free)
     problem = Problem(
         names=model.names,
@@ -178,14 +183,14 @@ def fit_cell(
         fixed=frozenset(model.names) - frozenset(free),
         retract=model.retract,
     )
-    fit = solve(problem, Settings(cost_tolerance=1e-9))
+    fit = solve(problem, Settings(cost_tolerance=1e-9, initial_damping=damping))
     return CellFit(
         x=fit.shared,
         spots=data.spots,
         block=data.block,
         scale=data.scale,
         wander=data.wander,
-        normals=model.normals(fit.shared, data.spots, bundle.W, data.block),
+        normals=bundle.normals(fit.shared),
         free=tuple(name for name in model.names if name in free),
         known=known,
         fit=fit,
@@ -202,6 +207,7 @@ class _Bundle:
     W: Array
     information: Array
     root: Array
+    last: list[tuple[Array, BlockNormals]] = field(default_factory=list)
 
     @classmethod
     def of(cls, model: CellModel, data: CellData, known: Knowledge, free: Collection[str]) -> _Bundle:
@@ -211,11 +217,16 @@ class _Bundle:
         W = data.spots.whitening(data.scale)
         return cls(model=model, data=data, known=known, W=W, information=information, root=_root(information))
 
+    def normals(self, x: Array) -> BlockNormals:
+        """Return those of the stretches at x (P,); the last are kept, as a fit mostly ends where it looked last."""
+        if not self.last or self.last[0][0] is not x:
+            self.last[:] = [(x, self.model.normals(x, self.data.spots, self.W, self.data.block))]
+        return self.last[0][1]
+
     def evaluate(self, x: Array, local: Array) -> Evaluation:
         """Return the normal equations at x (P,), and residuals whose squares are the cost."""
         del local
-        model, wander = self.model, self.data.wander
-        normals = model.normals(x, self.data.spots, self.W, self.data.block)
+        model, wander, normals = self.model, self.data.wander, self.normals(x)
         pull = model.difference(x, self.known.x)
         shape, off = shape_terms(model, x, self.known.shape)
         if wander is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +15,7 @@ from armsight.calibrate.cell.observations import CellRecording, Spots, robot_tim
 from armsight.columns import POSITION
 from armsight.fitting.groups import taken
 from armsight.geometry.poses import skew, stepped
-from armsight.kinematics import parameter_jacobian
+from armsight.kinematics import fk, parameter_jacobian
 from armsight.optics import INTRINSICS, Camera
 from armsight.optics.kernels.light_image import see_points
 from armsight.records.camera import PPM
@@ -118,38 +118,51 @@ class CellModel:
 
     def flange(self, x: Array, q: Array) -> Array:
         """Return T_base_flange (m, 4, 4) at readings q (m, n) as the nominal arm's gearing drives them."""
-        return self._flange(self.arm_vector(x), q, None)[0]
+        p = self.arm_vector(x)
+        return fk(self.arm.arm_at(p, None), self._driven(p, q)[0])
 
     def pixels(self, x: Array, spots: Spots) -> Array:
         """Return where each spot's light would be seen (m, 2); NaN where it would not."""
-        return self._seen(x, spots, derivatives=False)[0]
+        return np.asarray(self.pixels_of_all(x, spots)[np.arange(len(spots)), spots.light])
+
+    def pixels_of_all(self, x: Array, spots: Spots) -> Array:
+        """Return where each light would be seen (m, n, 2) by each spot's camera at its time; NaN where it would not."""
+        T = self.flange(x, self.recording.log.at(self.times_s(x, spots))[0])
+        X = T[:, None, :3, 3] + self.lights_m(x) @ T[:, :3, :3].transpose(0, 2, 1)  # (m, n, 3)
+        out = np.empty((*X.shape[:2], 2))
+        for side in self.sides:
+            rows = spots.side == side
+            out[rows] = self._view(x, side, X[rows].reshape(-1, 3))[0].reshape(-1, X.shape[1], 2)
+        return out
 
     def normals(self, x: Array, spots: Spots, whitening: Array, block: NDArray[np.intp]) -> BlockNormals:
         """Return the normal equations of spots in blocks (m,), numbered from 0 and in order."""
-        count = int(block[-1]) + 1
-        P = len(x)
+        count, P = int(block[-1]) + 1, len(x)
         A, g, chi2 = np.zeros((count, P, P)), np.zeros((count, P)), np.zeros(count)
         residuals = np.empty((len(spots), 2))
+        for k, (rows, r, J) in enumerate(self.stretches(x, spots, whitening, block)):
+            flat, residuals[rows] = J.reshape(-1, P), r
+            A[k], g[k], chi2[k] = flat.T @ flat, flat.T @ r.ravel(), r.ravel() @ r.ravel()
         edges = np.searchsorted(block, np.arange(count + 1))
-        b = 0
-        while b < count:
-            # so many stretches at once as make the derivatives fit into a processor's cache
-            end = max(int(np.searchsorted(edges, edges[b] + AT_ONCE, side="right")) - 1, b + 1)
-            rows = slice(edges[b], edges[end])
-            part = spots.take(np.arange(edges[b], edges[end]))
-            uv, J = self._seen(x, part)
-            residuals[rows] = np.einsum("mij,mj->mi", whitening[rows], uv - part.uv_px)
-            J = whitening[rows] @ J
-            for k in range(b, end):
-                flat = J[edges[k] - edges[b] : edges[k + 1] - edges[b]].reshape(-1, P)
-                r = residuals[edges[k] : edges[k + 1]].ravel()
-                A[k], g[k], chi2[k] = flat.T @ flat, flat.T @ r, r @ r
-            b = end
         return BlockNormals(A=A, g=g, chi2=chi2, count=2.0 * np.diff(edges), residuals=residuals)
 
-    def columns(self, x: Array, spots: Spots) -> tuple[Array, Array]:
-        """Return pixels (m, 2) and their derivatives (m, 2, P) by the parameters."""
-        return self._seen(x, spots)
+    def stretches(
+        self, x: Array, spots: Spots, whitening: Array, block: NDArray[np.intp]
+    ) -> Iterator[tuple[slice, Array, Array]]:
+        """Yield of each block its rows, whitened residuals (m, 2) and their derivatives (m, 2, P); blocks in order."""
+        edges = np.searchsorted(block, np.arange(int(block[-1]) + 2))
+        b = 0
+        while b < len(edges) - 1:
+            # so many stretches at once as make the derivatives fit into a processor's cache
+            end = max(int(np.searchsorted(edges, edges[b] + AT_ONCE, side="right")) - 1, b + 1)
+            first, rows = edges[b], slice(edges[b], edges[end])
+            part = spots.take(np.arange(edges[b], edges[end]))
+            uv, J = self.columns(x, part)
+            r, J = np.einsum("mij,mj->mi", whitening[rows], uv - part.uv_px), whitening[rows] @ J
+            for k in range(b, end):
+                own = slice(edges[k] - first, edges[k + 1] - first)
+                yield slice(edges[k], edges[k + 1]), r[own], J[own]
+            b = end
 
     def standing(self, x: Array, q: Array) -> tuple[Array, Array]:
         """Return pixels (k, V, n, 2) of all lights in all cameras where the arm stands at q (k, joints), and by x."""
@@ -167,7 +180,7 @@ class CellModel:
             covariance_px2=np.tile(np.eye(2), (m, 1, 1)),
         )
         rows = np.repeat(q, V * n, axis=0)
-        uv, J = self._seen_at(x, spots, rows, np.zeros_like(rows), derivatives=True)
+        uv, J = self._seen_at(x, spots, rows, np.zeros_like(rows))
         return uv.reshape(k, V, n, 2), J.reshape(k, V, n, 2, -1)
 
     def retract(self, x: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
@@ -208,19 +221,31 @@ class CellModel:
     def _flange(self, p: Array, q: Array, speed: Array | None) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Return T (m, 4, 4), its derivatives (m, 6, 5 n + 12), driven values, lever, scaled signs, and their speed."""
         n = self.arm.arm.n
-        values, give = self.arm.values(p, q), self.arm.give(p)
-        lever = self.arm.levers_m(p, values) if self.arm.sags else np.zeros_like(values)
-        T, own = parameter_jacobian(self.arm.arm_at(p, None), values + give * lever)
+        driven, values, lever = self._driven(p, q)
+        T, own = parameter_jacobian(self.arm.arm_at(p, None), driven)
         scaled = np.array([joint.sign for joint in self.arm.arm.joints]) * (1.0 + p[5 * n : 6 * n])
         moving = np.zeros_like(values) if speed is None else scaled * self.arm.values(p, speed)
         return T, own, values, lever, scaled, moving
 
-    def _seen(self, x: Array, spots: Spots, *, derivatives: bool = True) -> tuple[Array, Array]:
-        """Return pixels (m, 2) and derivatives (m, 2, P)."""
-        q, speed = self.recording.log.at(self.times_s(x, spots))
-        return self._seen_at(x, spots, q, speed, derivatives=derivatives)
+    def _driven(self, p: Array, q: Array) -> tuple[Array, Array, Array]:
+        """Return the joints' values (m, n) with what they give way, those that they are driven to, and the lever."""
+        values = self.arm.values(p, q)
+        lever = self.arm.levers_m(p, values) if self.arm.sags else np.zeros_like(values)
+        return values + self.arm.give(p) * lever, values, lever
 
-    def _seen_at(self, x: Array, spots: Spots, q: Array, speed: Array, *, derivatives: bool) -> tuple[Array, Array]:
+    def _view(self, x: Array, side: int, X: Array) -> tuple[Array, Array, Array]:
+        """Return pixels (m, 2) of points X (m, 3) in a camera, their slopes (m, 2, 3) by the point and by the lens."""
+        T = self.T_base_camera(x, side).inv().as_matrix()
+        out = np.empty((len(X), 2)), np.empty((len(X), 2, 3)), np.empty((len(X), 2, len(INTRINSICS)))
+        R, away = np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
+        see_points(self.camera(x, side).packed, R, away, X, *out)
+        return out
+
+    def columns(self, x: Array, spots: Spots) -> tuple[Array, Array]:
+        """Return pixels (m, 2) and their derivatives (m, 2, P) by the parameters."""
+        return self._seen_at(x, spots, *self.recording.log.at(self.times_s(x, spots)))
+
+    def _seen_at(self, x: Array, spots: Spots, q: Array, speed: Array) -> tuple[Array, Array]:
         """Return the same where the joints stand at q (m, n) and move at speed (m, n)."""
         m, P, n = len(spots), len(x), self.arm.arm.n
         p = self.arm_vector(x)
@@ -228,16 +253,10 @@ class CellModel:
         arms = T[:, :3, :3] @ self.lights_m(x)[spots.light][:, :, None]  # (m, 3, 1) from the flange to the light
         X = np.ascontiguousarray(T[:, :3, 3] + arms[:, :, 0])
         uv, slope, by_lens = np.empty((m, 2)), np.empty((m, 2, 3)), np.empty((m, 2, len(INTRINSICS)))
-        J = np.zeros((m, 2, P)) if derivatives else np.empty((0, 2, P))
+        J = np.zeros((m, 2, P))
         for side in self.sides:
             rows = np.flatnonzero(spots.side == side)
-            T_camera_base = self.T_base_camera(x, side).inv().as_matrix()
-            one, two, three = np.empty((len(rows), 2)), np.empty((len(rows), 2, 3)), np.empty((len(rows), 2, 10))
-            R, away = np.ascontiguousarray(T_camera_base[:3, :3]), np.ascontiguousarray(T_camera_base[:3, 3])
-            see_points(self.camera(x, side).packed, R, away, X[rows], one, two, three)
-            uv[rows], slope[rows], by_lens[rows] = one, two, three
-        if not derivatives:
-            return uv, J
+            uv[rows], slope[rows], by_lens[rows] = self._view(x, side, X[rows])
         # a point moves by dt + dw x arm where the flange does by (dt, dw)
         turned = own[:, 3:, : 5 * n]
         links = own[:, :3, : 5 * n] + np.cross(turned.transpose(0, 2, 1), arms.transpose(0, 2, 1)).transpose(0, 2, 1)

@@ -15,6 +15,7 @@ from armsight.calibrate.cell.assignment import (
     SHORTEST,
     NamedLights,
     assign,
+    best_pieces,
     moves,
     name_lights,
     places_on_flange,
@@ -41,7 +42,7 @@ from armsight.calibrate.cell.knowledge import (
 )
 from armsight.calibrate.cell.model import PER_CAMERA, CellModel, start_vector
 from armsight.calibrate.cell.observations import CellRecording, Spots
-from armsight.calibrate.cell.start import Start, best_pieces, delays, find_start
+from armsight.calibrate.cell.start import Start, delays, find_start
 from armsight.calibrate.cell.wander import JointDrift
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData
 from armsight.records import Progress, Target
@@ -62,6 +63,7 @@ POOR = 6e-4
 """Of the image's width: a start that leaves more is by another arm's model, more likely than not."""
 MAX_START_PX = 12.0
 """What a right start leaves at most: rolling shutters and what a nominal arm is wrong by."""
+COARSE_DAMPING = 1e-4
 FIRST_FREE = ("fx", "fy", "cx", "cy", "k1", "tx", "ty", "tz", "rx", "ry", "rz", "delay_s", "readout_s")
 FEWEST_SPOTS = 400
 FEWEST_LIT = 0.55
@@ -331,7 +333,7 @@ def _coarse(model: CellModel, x: Array, known: Knowledge, starts: Sequence[Start
     spread = float(np.median(spots.spread_px))
     first = (1.0 / spread,) * len(starts)  # of a pixel: what the nominal arm leaves, not the spots' own
     data = CellData(spots=spots, block=block, scale=first)
-    return fit_cell(model, x, data, (*free, *model.names[model.lights_at :]), known)
+    return fit_cell(model, x, data, (*free, *model.names[model.lights_at :]), known, COARSE_DAMPING)
 
 
 def _round(

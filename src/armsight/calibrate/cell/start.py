@@ -16,7 +16,7 @@ import scipy.linalg
 from scipy.spatial.transform import Rotation
 
 from armsight.arrays import Array, Index
-from armsight.calibrate.cell.assignment import extent_px
+from armsight.calibrate.cell.assignment import best_pieces
 from armsight.calibrate.cell.observations import JointLog, Spots
 from armsight.kinematics import Arm, fk
 
@@ -36,10 +36,8 @@ SETTLED = 1e-3
 FEW_ALTERNATIONS = 5
 STEPS_S = tuple(np.linspace(-0.12, 0.12, 7).tolist())
 """About each of them, in which the linear solution is looked for."""
-PIECES = 16
-"""Pieces of ways used at first, those with the most motion."""
-ROWS, QUICK_ROWS = 120, 40
-"""Spots used of each; while delays are tried, fewer."""
+QUICK_ROWS = 40
+"""Spots used of each piece while delays are tried."""
 QUICK_ALTERNATIONS = 40
 AS_ONE_M, AS_ONE_KEPT = 0.16, 2
 """Places along each axis of the flange at which all lights may be for a start; how many of them are gone on with."""
@@ -129,13 +127,6 @@ def _correlated(a: Array, b: Array) -> Array:
     """Return sum_i a[i + lag] b[i] for all lags from 1 - len(b) on."""
     n = len(a) + len(b) - 1
     return np.fft.irfft(np.fft.rfft(a, n) * np.fft.rfft(b[::-1], n), n)
-
-
-def best_pieces(spots: Spots, ways: Sequence[Index]) -> list[Index]:
-    """Return the pieces with the most motion, thinned."""
-    spread = [extent_px(spots.uv_px[rows]) * len(rows) for rows in ways]
-    best = sorted(range(len(ways)), key=lambda k: -spread[k])[:PIECES]
-    return [ways[k][np.linspace(0, len(ways[k]) - 1, min(ROWS, len(ways[k]))).astype(np.intp)] for k in best]
 
 
 def find_start(
@@ -293,22 +284,33 @@ class _Pieces:
 
     def matrix(self, lights: Array) -> Array:
         """Return P for known lights (normalised DLT)."""
-        own = np.concatenate([lights, np.ones((len(lights), 1))], axis=1)
-        H = ((own[:, :, None] * own[:, None, :]).ravel() @ self.products).reshape(4, 4, 4)
-        size = np.sqrt(np.trace(H[0, :3, :3]) / (3.0 * len(self.T))) + 1e-12
-        scale = np.array([size, size, size, 1.0])
-        H = H / (scale[:, None] * scale)
-        A = np.zeros((3, 4, 3, 4))
-        A[0, :, 0] = A[1, :, 1] = H[0]
-        A[0, :, 2] = A[2, :, 0] = -H[1]
-        A[1, :, 2] = A[2, :, 1] = -H[2]
-        A[2, :, 2] = H[3]
-        return np.asarray(np.linalg.eigh(A.reshape(12, 12))[1][:, 0].reshape(3, 4) / scale)
+        return self.of_sums(_squares(lights).ravel() @ self.products)
 
-    def remaining(self, P: Array, lights: Array) -> float:
-        """Return the median of what remains in the image."""
-        seen = self.places(lights) @ P[:, :3].T + P[:, 3]
-        return float(np.sqrt(np.median(((seen[:, :2] / seen[:, 2:] - self.xy) ** 2).sum(axis=1))))
+    def of_sums(self, sums: Array) -> Array:
+        """Return P (..., 3, 4) from the products' sums (..., 64), each weighted by its light's place."""
+        H = sums.reshape(*sums.shape[:-1], 4, 4, 4)
+        scale = np.ones((*sums.shape[:-1], 4))
+        size = np.sqrt(np.trace(H[..., 0, :3, :3], axis1=-2, axis2=-1) / (3.0 * len(self.T))) + 1e-12
+        scale[..., :3] = size[..., None]
+        H = H / (scale[..., :, None] * scale[..., None, :])[..., None, :, :]
+        A = np.zeros((*sums.shape[:-1], 3, 4, 3, 4))
+        A[..., 0, :, 0, :] = A[..., 1, :, 1, :] = H[..., 0, :, :]
+        A[..., 0, :, 2, :] = A[..., 2, :, 0, :] = -H[..., 1, :, :]
+        A[..., 1, :, 2, :] = A[..., 2, :, 1, :] = -H[..., 2, :, :]
+        A[..., 2, :, 2, :] = H[..., 3, :, :]
+        least = np.linalg.eigh(A.reshape(*sums.shape[:-1], 12, 12))[1][..., 0]
+        return np.asarray(least.reshape(*sums.shape[:-1], 3, 4) / scale[..., None, :])
+
+    def remaining(self, P: Array, places: Array) -> Array:
+        """Return the median (...) of what remains in the image of places (..., m, 3) by P (..., 3, 4)."""
+        seen = places @ P[..., :3].swapaxes(-1, -2) + P[..., None, :, 3]
+        return np.asarray(np.sqrt(np.median(((seen[..., :2] / seen[..., 2:] - self.xy) ** 2).sum(axis=-1), axis=-1)))
+
+
+def _squares(lights: Array) -> Array:
+    """Return the products (k, 4, 4) of each homogeneous place (k, 3) with itself."""
+    own = np.concatenate([lights, np.ones((len(lights), 1))], axis=1)
+    return np.asarray(own[:, :, None] * own[:, None, :])
 
 
 def _products(T: Array, xy: Array) -> Array:
@@ -322,12 +324,10 @@ def _products(T: Array, xy: Array) -> Array:
 def _as_one(pieces: _Pieces) -> list[Array]:
     """Return the best P as if all lights were at one place near the flange: rough, but never short of motion."""
     steps = np.linspace(-AS_ONE_M, AS_ONE_M, 5)
-    found = []
-    for place in np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3):
-        lights = np.tile(place, (len(pieces.products) // 16, 1))
-        P = pieces.matrix(lights)
-        found.append((P, pieces.remaining(P, lights)))
-    return [P for P, _ in sorted(found, key=lambda each: each[1])[:AS_ONE_KEPT]]
+    at = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    P = pieces.of_sums(_squares(at).reshape(len(at), 16) @ pieces.products.reshape(-1, 16, 64).sum(axis=0))
+    places = np.einsum("mij,pj->pmi", pieces.T[:, :3, :3], at) + pieces.T[:, :3, 3]
+    return list(P[np.argsort(pieces.remaining(P, places), kind="stable")[:AS_ONE_KEPT]])
 
 
 def _eliminated(T: Sequence[Array], xy: Sequence[Array], middle: Array) -> Array:
@@ -350,11 +350,11 @@ def _alternated(P: Array, pieces: _Pieces, turns: int) -> tuple[Array, Array, fl
             return None
         P = pieces.matrix(lights)
         if turn % FEW_ALTERNATIONS == 0:
-            rms = pieces.remaining(P, lights)
+            rms = float(pieces.remaining(P, pieces.places(lights)))
             if rms > (1.0 - SETTLED) * before:
                 return P, lights, rms
             before = rms
-    return P, lights, pieces.remaining(P, lights)
+    return P, lights, float(pieces.remaining(P, pieces.places(lights)))
 
 
 def _resected(pieces: _Pieces, places: Array, turns: int) -> tuple[Array, Array, float]:
@@ -369,7 +369,7 @@ def _resected(pieces: _Pieces, places: Array, turns: int) -> tuple[Array, Array,
             if (nearest == lights).all():
                 break
             lights = nearest
-        found.append((P, lights, pieces.remaining(P, lights)))
+        found.append((P, lights, float(pieces.remaining(P, pieces.places(lights)))))
     return min(found, key=lambda each: each[2])
 
 

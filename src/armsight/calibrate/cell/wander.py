@@ -40,13 +40,13 @@ class JointDrift:
     def reduced(self, normals: BlockNormals) -> Reduced:
         """Return the normal equations with the straying eliminated."""
         C, chol, right = self.system(normals)
-        solved = scipy.linalg.cho_solve_banded((chol, True), np.column_stack([C, right]), check_finite=False)
+        half = half_solved(chol, np.column_stack([C, right]))
         # the Schur complement: the straying goes as the boards' poses go from a bundle adjustment
         logdet = 2.0 * float(np.log(chol[0]).sum()) - self._log_precision()
         return Reduced(
-            A=normals.A.sum(axis=0) - C.T @ solved[:, :-1],
-            g=normals.g.sum(axis=0) - C.T @ solved[:, -1],
-            square=float(normals.chi2.sum() - right @ solved[:, -1]),
+            A=normals.A.sum(axis=0) - half[:, :-1].T @ half[:, :-1],
+            g=normals.g.sum(axis=0) - half[:, :-1].T @ half[:, -1],
+            square=float(normals.chi2.sum() - half[:, -1] @ half[:, -1]),
             logdet=logdet,
         )
 

@@ -282,7 +282,8 @@ def _explain(
     odds -= 0.0 if cause.unit else 0.5 * BENT * gain
     shapes = [V, *(W * cause.width for W in cause.same)]
     free = max(int((values > 2.0).sum()), 1)
-    least = free * scipy.special.fdtri(free, sums.noise.dof, 1.0 - FALSE_ALARM)
+    # the quantile last: few runs need it, and to load it takes as long as 50 pairs
+    significant = odds > LEAST_ODDS and gain > free * scipy.special.fdtri(free, sums.noise.dof, 1.0 - FALSE_ALARM)
     out = Finding(
         cause=cause,
         estimate=cause.width * a,
@@ -291,7 +292,7 @@ def _explain(
         evidence=odds,
         effect_m=max(_effect(evidence.shift_m2, W @ a, evidence.frames) for W in shapes),
         effect_rad=max(_effect(evidence.shift_rad2, W @ a, evidence.frames) for W in shapes),
-        significant=bool(gain > least and odds > LEAST_ODDS),
+        significant=bool(significant),
         second_moment=np.mean([W @ (np.outer(a, a) + C) @ W.T for W in shapes], axis=0),
         since_s=since_s,
     )

@@ -15,6 +15,7 @@ from armsight.file_names import MEASURE, REPORT
 from armsight.measure.consistency.findings import Consistency
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.measure.results import CameraPart, MeasureResult
+from armsight.measure.track import PackedPoses
 from armsight.ops.measurement.outputs import Outputs
 from armsight.optics import ZoomState
 from armsight.records import Frame, PoseStatus, Progress, TargetPose
@@ -58,7 +59,7 @@ class Collector:
 
     def __init__(self, setup: Setup, world: World | None = None) -> None:
         self._setup, self._world = setup, world
-        self._poses: list[TargetPose] = []
+        self._poses = PackedPoses()
         self._residuals: dict[str, list[Array]] = {name: [] for name in setup.rig.names}
         self._pictures: Counter[str] = Counter()
         self._showing: Counter[str] = Counter()
@@ -67,7 +68,7 @@ class Collector:
         self._samples: dict[str, tuple[Sample, ...]] = {}
 
     @property
-    def poses(self) -> list[TargetPose]:
+    def poses(self) -> PackedPoses:
         """The poses so far, one per pair."""
         return self._poses
 
@@ -81,7 +82,7 @@ class Collector:
 
     def again(self, moments: Iterable[Measured], outputs: Outputs) -> None:
         """Take all moments as they are solved anew, and write them: the images shown stay."""
-        self._poses.clear()
+        self._poses = PackedPoses()
         self._showing.clear()
         self._every, self._n_residuals = 1, 0
         for rows in self._residuals.values():

@@ -54,7 +54,7 @@ def measure_free(
     at_s, rate_hz = (None, when) if isinstance(when, int | float) else (when, None)
     done = measure_free_running(setup, streams, at_s, rate_hz, progress)
     ms = (time.perf_counter() - start_s) / MS / sum(len(stream.t_s) for stream in streams)
-    poses = [moved_to(one.pose, world) for one in done.poses]
+    poses = tuple(moved_to(one.pose, world) for one in done.poses)
     if all(pose.status is PoseStatus.LOST for pose in poses):
         cure = f"Check that the times of --at are those of the {setup.rig.names[0]} camera's stamps"
         raise NotEnoughData("none of the times asked for is near a view", consequence="There is no pose", cure=cure)

@@ -6,8 +6,9 @@ import hashlib
 import math
 from array import array
 from collections import Counter
-from collections.abc import MutableSequence, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -35,7 +36,7 @@ from armsight.measure.results import (
     OtherCause,
     PoseDeviations,
 )
-from armsight.measure.track import PoseTrack
+from armsight.measure.track import PackedPoses, PoseTrack
 from armsight.optics import SIDES, Rig
 from armsight.records import Points, PoseStatus, Spots, Target, TargetPose
 from armsight.records.result_parts import PoseStd
@@ -177,15 +178,13 @@ class Outputs:
         if self._folder is not None:
             self._spots.write(t_s, side, names, spots)
 
-    def settle(self, poses: MutableSequence[TargetPose], *, inconsistent: bool) -> None:
+    def settle(self, poses: PackedPoses, *, inconsistent: bool) -> None:
         """Give all rows, in place too, the status of the verdict on their run; to be called once, when it has ended.
 
         While it goes a row only knows what was known by then.
         """
-        changed = 0
-        for i, pose in enumerate(poses):
-            poses[i] = finalise(pose, inconsistent=inconsistent)
-            changed += poses[i] is not pose
+        other = PoseStatus.OK if inconsistent else PoseStatus.DOUBTFUL
+        changed = poses.restate(other, partial(finalise, inconsistent=inconsistent))
         if not changed:
             return
         if self._folder is not None:
@@ -224,7 +223,7 @@ class Outputs:
             consistency=consistency_output(consistency),
             made_with=made_with(setup.rig, setup.target),
             grounds=grounds,
-            poses=PoseTrack(poses=tuple(poses)),
+            poses=PoseTrack(poses=poses),
             n_aside=n_aside or None,
             **more,
         )
