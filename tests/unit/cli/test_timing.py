@@ -35,12 +35,12 @@ def place(t: float) -> np.ndarray:
     return np.asarray(LIGHTS @ turn.T + [x, y, z])
 
 
-def pixels(t: float, side: int, lights: int) -> np.ndarray:
+def pixels(t: float, side: int, lights: int, readout_s: float = READOUT_S) -> np.ndarray:
     """Where the lights (n, 2) are in a frame of the left clock's time t."""
     uv = np.full((lights, 2), CY)
     for _ in range(6):
         for i in range(lights):
-            X = place(t + READOUT_S * (uv[i, 1] / (HEIGHT - 1) - 0.5))[i] - [BASELINE * side, 0.0, 0.0]
+            X = place(t + readout_s * (uv[i, 1] / (HEIGHT - 1) - 0.5))[i] - [BASELINE * side, 0.0, 0.0]
             uv[i] = FOCAL * X[:2] / X[2] + [CX, CY]
     return uv
 
@@ -66,7 +66,7 @@ def test_exchanged_views_are_said(armsight: Run, scene: Any, tmp_path: Path) -> 
             ]
         (tmp_path / f"{name}.csv").write_text(heads + "\n".join(rows) + "\n")
         for k in range(10):
-            cv2.imwrite(str(tmp_path / name / f"frame{k}.png"), draw(pixels(0.31 * k, side, 3), rng))
+            cv2.imwrite(str(tmp_path / name / f"frame{k}.png"), draw(pixels(0.31 * k, side, 3, 0.0), rng))
     out = ["--rig", scene.folder / "rig.yaml", "-o", tmp_path / "out.yaml"]
     for words in (
         ["timing", "--left-spots", tmp_path / "right.csv", "--right-spots", tmp_path / "left.csv"],

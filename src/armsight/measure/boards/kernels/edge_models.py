@@ -22,12 +22,12 @@ apart, do not push each other out of it. They are filled up with zeros to a numb
 FLAT, FLAT_PX = 3.5, 0.5
 """A pixel so many blurs, and so many px more, from both edges has its quarter's own level to 5e-4 of the contrast."""
 RATIONAL = np.float32(0.3275911 * 0.7071067811865476)
-ERF_1, ERF_2, ERF_3, ERF_4, ERF_5 = np.float32((0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429))
+ERF_1, ERF_2, ERF_3, ERF_4, ERF_5 = map(np.float32, (0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429))
 """Of the rational approximation of erf(z / sqrt(2)) in _edge."""
-TERM_2, TERM_3, TERM_4, TERM_5, TERM_6 = np.float32((1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0, 1.0 / 720.0))
+TERM_2, TERM_3, TERM_4, TERM_5, TERM_6 = map(np.float32, (1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0, 1.0 / 720.0))
 """Of the exponential's series. Divisions take half of a fit's time if they are left in: they are made ahead."""
 # in single precision, as windows are: one number of double precision makes a loop one, at twice the time
-NIL, ONE, HALF, LEAST, BY_64, TINY = np.float32((0.0, 1.0, 0.5, -40.0, 1.0 / 64.0, 1e-12))
+NIL, ONE, HALF, LEAST, BY_64, TINY = map(np.float32, (0.0, 1.0, 0.5, -40.0, 1.0 / 64.0, 1e-12))
 PEAK = np.float32(0.7978845608028654)
 """sqrt(2 / pi): slope of erf(d / (sqrt(2) s)) at d = 0, times s."""
 
