@@ -122,7 +122,7 @@ def looked_at_from_near(page: Any) -> None:
 def teach(page: Any, console: Any) -> None:
     """Take three places, with the jog keys between them."""
     console.measuring(page)
-    console.robot_says(page, "stands")
+    console.rests(page)
     page.locator("[data-testid=override]").fill("100")
     page.click("[data-testid=jog-base]")
     for taken, key in enumerate((None, "base:2:1", "base:1:1"), start=1):

@@ -79,11 +79,6 @@ def exchanged(T: Array) -> Array:
     return out
 
 
-def inverted() -> Wrong:
-    T = scene.T_FLANGE_CAMERA.as_matrix()
-    return Wrong(cause="hand-eye", mount=T @ T)  # what is believed is the inverse: true = inverse^-1, from inverse
-
-
 WRONG: dict[str, Wrong] = {
     **{f"turned {deg} deg about {axis}": turned(axis, deg) for deg in (5, 10, 20, 45, 90, 135, 180) for axis in "xyz"},
     "50 mm aside": Wrong(cause="hand-eye", mount=placed((0.03, -0.04, 0.0))),

@@ -5,26 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import UsageError
 from armsight.ops.conversion import convert_poses, convert_rig
-from armsight.optics import Camera, Rig, RigKind
+from armsight.optics import Camera
 from armsight.optics.mirrors import Mirrors
 from armsight.store import read_poses, read_rig, write_rig
 from refusals import refuses
 
 CAMERA = Camera.pinhole(640, 480, 612.5, 611.0, 318.2, 241.7, distortion=(-0.21, 0.07, 1e-4, -2e-4, 0.0))
-
-
-def rig() -> Rig:
-    return Rig(
-        kind=RigKind.STEREO,
-        left=CAMERA,
-        right=Camera.pinhole(640, 480, 615.0, 614.0, 322.0, 238.0, distortion=(-0.2, 0.06, 0.0, 1e-4, 0.0)),
-        T_rig_left=RigidTransform.identity(),
-        T_rig_right=RigidTransform.from_components([0.12, 0.001, -0.002], Rotation.from_rotvec([0.01, -0.05, 0.002])),
-    )
 
 
 def test_a_mirror_rig_goes_out_as_two_pinholes(tmp_path: Path) -> None:
